@@ -2,13 +2,17 @@
 // LU factors of small dense matrices by elimination with partial pivoting, a column at a time: no blocks and no calls,
 // so that LAPACK is faster only from n ≈ 64 on, and the same operations in the same order on every processor.
 
+#include <algorithm>
 #include <cassert>
 #include <cmath>
 #include <complex>
 #include <cstddef>
+#include <numeric>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "linear/side_by_side.hpp"
 #include "weights.hpp"
 
 namespace invariode {
@@ -125,17 +129,55 @@ class Stretches<std::complex<double>> {
   std::vector<double> re_, im_;
 };
 
+/// A row of C columns side by side, in registers: real parts, then imaginary parts if there are any.
+template <class Scalar, std::size_t C>
+struct SideBySide {
+  static constexpr bool complex = !std::is_same_v<Scalar, double>;
+  static constexpr std::size_t doubles = complex ? 2 * C : C;
+  double x[doubles];
+
+  void set(std::size_t c, Scalar value) {
+    x[c] = std::real(value);
+    if constexpr (complex) x[C + c] = std::imag(value);
+  }
+  [[nodiscard]] Scalar operator[](std::size_t c) const {
+    if constexpr (complex)
+      return {x[c], x[C + c]};
+    else
+      return x[c];
+  }
+  void take(const double* from) {
+    for (std::size_t i = 0; i < doubles; ++i) x[i] = from[i];
+  }
+  void put(double* to) const {
+    for (std::size_t i = 0; i < doubles; ++i) to[i] = x[i];
+  }
+  /// Subtracts a times another row.
+  void subtract(Scalar a, const SideBySide& other) {
+    const double u = std::real(a), v = std::imag(a);
+    for (std::size_t c = 0; c < C; ++c) {
+      if constexpr (complex) {
+        x[c] -= other.x[c] * u - other.x[C + c] * v;
+        x[C + c] -= other.x[c] * v + other.x[C + c] * u;
+      } else {
+        x[c] -= other.x[c] * u;
+      }
+    }
+  }
+};
+
 /// P A = L U, in the place of A.
 template <class Scalar>
 class DenseLu {
  public:
-  explicit DenseLu(std::size_t n) : n_(n), a_(n * n), swapped_with_(n), x_(n) {}
+  explicit DenseLu(std::size_t n) : n_(n), a_(n * n), from_(n), x_(n), rows_(2 * most_side_by_side * n) {}
 
   void clear() { a_.clear(); }
   void add(std::size_t i, std::size_t j, Scalar value) { a_.add(place(i, j), value); }
 
   /// Replaces A by its factors, two columns at a time. Returns false if it is singular, or not finite.
   [[nodiscard]] bool factor() {
+    std::iota(from_.begin(), from_.end(), std::size_t{0});
     for (std::size_t k = 0; k < n_; k += 2) {
       if (!make_column(k)) return false;
       if (k + 1 == n_) break;
@@ -146,20 +188,10 @@ class DenseLu {
     return a_.finite();
   }
 
-  void solve(Scalar* b) {
-    for (std::size_t k = 0; k < n_; ++k) {
-      std::swap(b[k], b[swapped_with_[k]]);
-      x_.set(k, b[k]);
-    }
-    std::size_t k = 0;
-    for (; k + 2 <= n_; k += 2) eliminate_two(k, x_, 0);
-    for (k = n_; k >= 2; k -= 2) {
-      const Scalar last = substituted(k - 1, b);
-      x_.subtract(k - 2, last, a_, place(k - 2, k - 1));
-      const Scalar before = substituted(k - 2, b);
-      x_.subtract(0, k - 2, last, place(0, k - 1), before, place(0, k - 2), a_);
-    }
-    if (k == 1) substituted(0, b);
+  /// B becomes A⁻¹ B, m columns of n numbers one behind the other.
+  void solve(Scalar* b, std::size_t m) {
+    side_by_side(m,
+                 [&]<std::size_t C>(std::size_t j, Count<C>) { solve_few(b + j * n_, Count<(C == 3 ? 4 : C)>(), C); });
   }
 
  private:
@@ -176,6 +208,47 @@ class DenseLu {
     a_.set(place(k, k), pivot);
     a_.divide(place(k, k) + 1, n_ - k - 1, pivot);
     return true;
+  }
+  /// One column, along which the instructions work.
+  void solve_few(Scalar* b, Count<1> /*room*/, std::size_t /*columns*/) {
+    for (std::size_t k = 0; k < n_; ++k) x_.set(k, b[from_[k]]);
+    std::size_t k = 0;
+    for (; k + 2 <= n_; k += 2) eliminate_two(k, x_, 0);
+    for (k = n_; k >= 2; k -= 2) {
+      const Scalar last = substituted(k - 1, b);
+      x_.subtract(k - 2, last, a_, place(k - 2, k - 1));
+      const Scalar before = substituted(k - 2, b);
+      x_.subtract(0, k - 2, last, place(0, k - 1), before, place(0, k - 2), a_);
+    }
+    if (k == 1) substituted(0, b);
+  }
+  /// Several columns, across which they work: an entry takes its terms in the order of elimination. Three have the room
+  /// of four, the first of them twice.
+  template <std::size_t C>
+  void solve_few(Scalar* __restrict b, Count<C> /*room*/, std::size_t columns) {
+    constexpr std::size_t height = SideBySide<Scalar, C>::doubles;
+    const std::size_t n = n_;
+    double* const rows = rows_.data();
+    SideBySide<Scalar, C> x, other;
+    for (std::size_t i = 0; i < n; ++i) {
+      for (std::size_t c = 0; c < C; ++c) x.set(c, b[(c < columns ? c : 0) * n + from_[i]]);
+      for (std::size_t k = 0; k < i; ++k) {
+        other.take(rows + k * height);
+        x.subtract(a_[place(i, k)], other);
+      }
+      x.put(rows + i * height);
+    }
+    for (std::size_t i = n; i-- > 0;) {
+      x.take(rows + i * height);
+      for (std::size_t k = n; --k > i;) {
+        other.take(rows + k * height);
+        x.subtract(a_[place(i, k)], other);
+      }
+      for (std::size_t c = 0; c < C; ++c) x.set(c, Stretches<Scalar>::divided(x[c], a_[place(i, i)]));
+      x.put(rows + i * height);
+      for (std::size_t c = 0; c < C; ++c)
+        if (c < columns) b[c * n + i] = x[c];
+    }
   }
   /// Subtracts x_k times column k of L from the x below, then x_{k+1} times the next one. x begins at that place.
   void eliminate_two(std::size_t k, Numbers& x, std::size_t at) {
@@ -194,7 +267,7 @@ class DenseLu {
     std::size_t largest = k;
     for (std::size_t i = k + 1; i < n_; ++i)
       if (a_.size_of(place(i, k)) > a_.size_of(place(largest, k))) largest = i;
-    swapped_with_[k] = largest;
+    std::swap(from_[k], from_[largest]);
     if (largest != k)
       for (std::size_t j = 0; j < n_; ++j) a_.swap(place(k, j), place(largest, j));
     const double size = a_.size_of(place(k, k));
@@ -203,8 +276,9 @@ class DenseLu {
 
   std::size_t n_;
   Numbers a_;
-  std::vector<std::size_t> swapped_with_;
+  std::vector<std::size_t> from_;  // the rows of A in the order of their pivots
   Numbers x_;
+  std::vector<double> rows_;  // of columns side by side
 };
 
 }  // namespace invariode

@@ -89,7 +89,7 @@ class DenseByColumns final : public Factors<Scalar> {
     return lu_.factor();
   }
 
-  void solve(Scalar* b) override { lu_.solve(b); }
+  void solve(Scalar* b, std::size_t m) override { lu_.solve(b, m); }
 
  private:
   DenseLu<Scalar> lu_;
@@ -105,23 +105,16 @@ class DenseInBlocks final : public Factors<Scalar> {
 
   bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) override {
     assert(jacobian.n() == n_);
-    re_.resize(height_ * (n_ + 1));
+    re_.resize(height_ * (n_ + most_side_by_side));
     if constexpr (complex) im_.resize(re_.size());
     assemble_columns(mass, c, jacobian, height_, [this](std::size_t at, Scalar value) { set(at, value); });
     return kernel_.factor(columns(), exchanged_with_.data()) && all_finite(re_.data(), height_ * n_) &&
            all_finite(im_.data(), complex ? height_ * n_ : 0);
   }
 
-  void solve(Scalar* b) override {
-    const std::size_t last = height_ * n_;
-    for (std::size_t i = 0; i < n_; ++i) set(last + i, b[i]);
-    kernel_.solve(columns(), exchanged_with_.data());
-    for (std::size_t i = 0; i < n_; ++i) {
-      if constexpr (complex)
-        b[i] = {re_[last + i], im_[last + i]};
-      else
-        b[i] = re_[last + i];
-    }
+  void solve(Scalar* b, std::size_t m) override {
+    for (; m > most_side_by_side; m -= most_side_by_side, b += most_side_by_side * n_) solve_few(b, most_side_by_side);
+    solve_few(b, m);
   }
 
  private:
@@ -131,6 +124,19 @@ class DenseInBlocks final : public Factors<Scalar> {
     const std::size_t height =
         (n + elimination::row_multiple - 1) / elimination::row_multiple * elimination::row_multiple;
     return height % 64 == 0 ? height + elimination::row_multiple : height;
+  }
+  void solve_few(Scalar* b, std::size_t m) {
+    for (std::size_t j = 0; j < m; ++j)
+      for (std::size_t i = 0; i < n_; ++i) set((n_ + j) * height_ + i, b[j * n_ + i]);
+    kernel_.solve(columns(), exchanged_with_.data(), m);
+    for (std::size_t j = 0; j < m; ++j)
+      for (std::size_t i = 0; i < n_; ++i) {
+        const std::size_t at = (n_ + j) * height_ + i;
+        if constexpr (complex)
+          b[j * n_ + i] = {re_[at], im_[at]};
+        else
+          b[j * n_ + i] = re_[at];
+      }
   }
   [[nodiscard]] elimination::Columns columns() {
     return {.n = n_, .height = height_, .re = re_.data(), .im = complex ? im_.data() : nullptr};
@@ -166,10 +172,12 @@ class DenseByLapack final : public Factors<Scalar> {
     return finite(lu_) && factor_columns(0, n_);
   }
 
-  void solve(Scalar* b) override {
+  /// One column at a time: for several, a BLAS may sum in another order.
+  void solve(Scalar* b, std::size_t m) override {
     char as_it_is = 'N';
     int one = 1, info = 0;
-    lapack_.solve(&as_it_is, &n_, &one, lu_.data(), &n_, pivots_.data(), b, &n_, &info);
+    for (std::size_t j = 0; j < m; ++j, b += n_)
+      lapack_.solve(&as_it_is, &n_, &one, lu_.data(), &n_, pivots_.data(), b, &n_, &info);
   }
 
  private:
@@ -243,9 +251,9 @@ class BandedByRows final : public Factors<Scalar> {
     return finite(A_->entries()) && A_->factor();
   }
 
-  void solve(Scalar* b) override {
+  void solve(Scalar* b, std::size_t m) override {
     assert(A_);
-    A_->solve(b);
+    A_->solve(b, m);
   }
 
  private:
@@ -277,10 +285,11 @@ class BandedByLapack final : public Factors<Scalar> {
     return info == 0;
   }
 
-  void solve(Scalar* b) override {
+  void solve(Scalar* b, std::size_t m) override {  // see DenseByLapack
     char as_it_is = 'N';
     int one = 1, info = 0;
-    lapack_.solve_band(&as_it_is, &n_, &lower_, &upper_, &one, lu_.data(), &rows_, pivots_.data(), b, &n_, &info);
+    for (std::size_t j = 0; j < m; ++j, b += n_)
+      lapack_.solve_band(&as_it_is, &n_, &lower_, &upper_, &one, lu_.data(), &rows_, pivots_.data(), b, &n_, &info);
   }
 
  private:
@@ -313,7 +322,7 @@ class SparseByFronts final : public Factors<Scalar> {
     return finite(A_) && lu_.factor(A_);
   }
 
-  void solve(Scalar* b) override { lu_.solve(b); }
+  void solve(Scalar* b, std::size_t m) override { lu_.solve(b, m); }
 
  private:
   void analyse(const Matrix* mass, const Matrix& jacobian) {

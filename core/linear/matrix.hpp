@@ -126,7 +126,7 @@ struct Lapack {
   [[nodiscard]] const LapackOf<std::complex<double>>& of(std::complex<double>) const { return complex; }
 };
 
-/// LU factors of A = M − c J, where c is real or complex, and solutions of A x = b with them.
+/// LU factors of A = M − c J, where c is real or complex, and solutions of A X = B with them.
 template <class Scalar>
 class Factors {
  public:
@@ -137,7 +137,8 @@ class Factors {
 
   /// `mass` null: the identity. False: A is singular, or not finite.
   [[nodiscard]] virtual bool factor(const Matrix* mass, Scalar c, const Matrix& jacobian) = 0;
-  virtual void solve(Scalar* b) = 0;
+  /// B becomes A⁻¹ B: m columns of n numbers, one behind the other, each with the bits that it has alone.
+  virtual void solve(Scalar* b, std::size_t m = 1) = 0;
 };
 
 using Factorization = Factors<double>;

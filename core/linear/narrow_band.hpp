@@ -3,11 +3,15 @@
 // and in a narrow band a call takes longer than its work.
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
 #include <complex>
 #include <cstddef>
+#include <type_traits>
 #include <vector>
+
+#include "linear/side_by_side.hpp"
 
 namespace invariode {
 
@@ -57,34 +61,51 @@ class NarrowBand {
     return true;
   }
 
-  /// b becomes A⁻¹ b. What a component waits for, the one before it, is at hand: not on its way through memory.
-  void solve(Scalar* b) const {
+  /// B becomes A⁻¹ B, m columns of n numbers one behind the other: complex ones one by one, whose products leave no
+  /// time to wait.
+  void solve(Scalar* b, std::size_t m) const {
     if (n_ == 0) return;
-    Scalar last = b[0];
-    for (std::size_t k = 0; k + 1 < n_; ++k) {
-      if (const std::size_t p = pivots_[k]; p != k) {
-        b[k] = last;
-        std::swap(b[k], b[p]);
-        last = b[k];
-      }
-      b[k] = last * inverse_[k];
-      const Scalar* multiplier = multipliers_.data() + k * lower_;
-      const std::size_t below = std::min(lower_, n_ - 1 - k);
-      for (std::size_t i = 1; i < below; ++i) b[k + 1 + i] -= multiplier[i] * last;
-      last = lower_ > 0 ? b[k + 1] - multiplier[0] * last : b[k + 1];
-    }
-    b[n_ - 1] = last = last * inverse_[n_ - 1];
-    for (std::size_t k = n_ - 1; k-- > 0;) {
-      const Scalar* U = rows_.data() + k * width_;
-      Scalar sum = b[k];
-      for (std::size_t j = std::min(width_, n_ - k); j-- > 2;) sum -= U[j] * b[k + j];
-      b[k] = last = width_ > 1 ? sum - U[1] * last : sum;
-    }
+    if constexpr (std::is_same_v<Scalar, double>)
+      side_by_side(m, [&]<std::size_t C>(std::size_t j, Count<C>) { solve<C>(b + j * n_); });
+    else
+      for (std::size_t j = 0; j < m; ++j) solve<1>(b + j * n_);
   }
 
  private:
   static double size(double a) { return std::abs(a); }
   static double size(const std::complex<double>& a) { return std::abs(a.real()) + std::abs(a.imag()); }
+
+  /// What a component waits for, the one before it, is at hand: not on its way through memory.
+  template <std::size_t C>
+  void solve(Scalar* b) const {
+    std::array<Scalar, C> last;
+    for (std::size_t c = 0; c < C; ++c) last[c] = b[c * n_];
+    for (std::size_t k = 0; k + 1 < n_; ++k) {
+      const std::size_t p = pivots_[k], below = std::min(lower_, n_ - 1 - k);
+      const Scalar* multiplier = multipliers_.data() + k * lower_;
+      for (std::size_t c = 0; c < C; ++c) {
+        Scalar* x = b + c * n_;
+        if (p != k) {
+          x[k] = last[c];
+          std::swap(x[k], x[p]);
+          last[c] = x[k];
+        }
+        x[k] = last[c] * inverse_[k];
+        for (std::size_t i = 1; i < below; ++i) x[k + 1 + i] -= multiplier[i] * last[c];
+        last[c] = lower_ > 0 ? x[k + 1] - multiplier[0] * last[c] : x[k + 1];
+      }
+    }
+    for (std::size_t c = 0; c < C; ++c) b[c * n_ + n_ - 1] = last[c] = last[c] * inverse_[n_ - 1];
+    for (std::size_t k = n_ - 1; k-- > 0;) {
+      const Scalar* U = rows_.data() + k * width_;
+      for (std::size_t c = 0; c < C; ++c) {
+        Scalar* x = b + c * n_;
+        Scalar sum = x[k];
+        for (std::size_t j = std::min(width_, n_ - k); j-- > 2;) sum -= U[j] * x[k + j];
+        x[k] = last[c] = width_ > 1 ? sum - U[1] * last[c] : sum;
+      }
+    }
+  }
 
   Scalar* row(std::size_t i) { return rows_.data() + i * width_; }
 

@@ -83,7 +83,7 @@ std::vector<int> without_zero_diagonal(const std::vector<std::vector<int>>& rows
 class PatternFactors {
  public:
   PatternFactors(std::int64_t k, std::vector<std::int64_t> places)
-      : places_(std::move(places)), k_(static_cast<std::size_t>(k)), values_(places_.size()), column_(k_) {
+      : places_(std::move(places)), k_(static_cast<std::size_t>(k)), values_(places_.size()) {
     std::vector<std::vector<int>> rows(k_);
     for (const std::int64_t p : places_) rows[static_cast<std::size_t>(p % k)].push_back(static_cast<int>(p / k));
     place_ = without_zero_diagonal(rows);
@@ -114,11 +114,12 @@ class PatternFactors {
     if (place_.empty() || !all_finite(numbers, values_.size())) return false;
     for (std::size_t e = 0; e < source_.size(); ++e) values_[e] = numbers[source_[e]];
     if (!lu_.factor(values_)) return false;
-    for (std::size_t j = 0; j < m; ++j) {
-      for (std::size_t i = 0; i < k_; ++i) column_[static_cast<std::size_t>(place_[i])] = B[i * m + j];
-      lu_.solve(column_.data());
-      for (std::size_t i = 0; i < k_; ++i) B[i * m + j] = column_[i];
-    }
+    columns_.resize(k_ * m);
+    for (std::size_t j = 0; j < m; ++j)
+      for (std::size_t i = 0; i < k_; ++i) columns_[j * k_ + static_cast<std::size_t>(place_[i])] = B[i * m + j];
+    lu_.solve(columns_.data(), m);
+    for (std::size_t j = 0; j < m; ++j)
+      for (std::size_t i = 0; i < k_; ++i) B[i * m + j] = columns_[j * k_ + i];
     return all_finite(B, k_ * m);
   }
 
@@ -127,7 +128,7 @@ class PatternFactors {
   std::size_t k_;
   std::vector<int> place_;           // of the rows of A among those of what is factored; none: A is singular
   std::vector<std::size_t> source_;  // the entry among `places` of each value
-  std::vector<double> values_, column_;
+  std::vector<double> values_, columns_;
   SparseLu<double> lu_;
 };
 

@@ -3,12 +3,14 @@
 #include <Eigen/OrderingMethods>
 #include <Eigen/SparseCore>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <complex>
 #include <numeric>
 #include <utility>
 
 #include "linear/index.hpp"
+#include "linear/side_by_side.hpp"
 
 namespace invariode {
 namespace {
@@ -437,44 +439,59 @@ void SparseLu<Scalar>::keep(std::size_t pivots, bool root) {
 }
 
 template <class Scalar>
-void SparseLu<Scalar>::solve(Scalar* b) {
+void SparseLu<Scalar>::solve(Scalar* b, std::size_t m) {
+  side_by_side(m, [&]<std::size_t C>(std::size_t j, Count<C>) { solve_few<C>(b + j * tree_.place.size()); });
+}
+
+template <class Scalar>
+template <std::size_t C>
+void SparseLu<Scalar>::solve_few(Scalar* b) {
+  using Group = std::array<Scalar, C>;
   const std::size_t n = tree_.place.size();
-  x_.resize(n);
-  y_.resize(n);
-  for (std::size_t i = 0; i < n; ++i) x_[at(tree_.place[i])] = b[i];
-  std::size_t next = 0;  // of y: one for each pivot
+  const auto subtract = [](Scalar* __restrict from, std::size_t rows, const Scalar* __restrict l, const Group& x) {
+    for (std::size_t i = 0; i < rows; ++i)
+      for (std::size_t c = 0; c < C; ++c) from[i * C + c] = minus_product(from[i * C + c], l[i], x[c]);
+  };
+  const auto group = [](const Scalar* x) {
+    Group g;
+    std::copy_n(x, C, g.begin());
+    return g;
+  };
+  x_.resize(std::max(x_.size(), n * C));
+  y_.resize(std::max(y_.size(), n * C));
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t c = 0; c < C; ++c) x_[at(tree_.place[i]) * C + c] = b[c * n + i];
+  std::size_t next = 0;  // of y: one group for each pivot
   for (const Front& one : fronts_) {
     const int* rows = labels_.data() + one.labels;
-    front_.resize(std::max(front_.size(), one.rows));
+    front_.resize(std::max(front_.size(), one.rows * C));
     Scalar* x = front_.data();
-    for (std::size_t i = 0; i < one.rows; ++i) x[i] = x_[at(rows[i])];
+    for (std::size_t i = 0; i < one.rows; ++i) std::copy_n(&x_[at(rows[i]) * C], C, x + i * C);
     for (std::size_t p = 0; p < one.pivots; ++p) {
       const Scalar* l = factors_.data() + one.values + p * one.rows;
-      const Scalar value = x[p];
-      for (std::size_t i = p + 1; i < one.rows; ++i) x[i] = minus_product(x[i], l[i], value);
+      subtract(x + (p + 1) * C, one.rows - p - 1, l + p + 1, group(x + p * C));
     }
-    std::copy_n(x, one.pivots, y_.data() + next);
-    for (std::size_t i = one.pivots; i < one.rows; ++i) x_[at(rows[i])] = x[i];
+    std::copy_n(x, one.pivots * C, y_.data() + next * C);
+    for (std::size_t i = one.pivots; i < one.rows; ++i) std::copy_n(x + i * C, C, &x_[at(rows[i]) * C]);
     next += one.pivots;
   }
   for (auto front = fronts_.rbegin(); front != fronts_.rend(); ++front) {
     const Front& one = *front;
     next -= one.pivots;
     const int* columns = labels_.data() + one.labels + one.rows;
-    Scalar* y = y_.data() + next;
+    Scalar* y = y_.data() + next * C;
     const Scalar* u = factors_.data() + one.values + one.pivots * one.rows;
-    for (std::size_t j = one.pivots; j < one.columns; ++j, u += one.pivots) {
-      const Scalar value = x_[at(columns[j])];
-      for (std::size_t p = 0; p < one.pivots; ++p) y[p] = minus_product(y[p], u[p], value);
-    }
+    for (std::size_t j = one.pivots; j < one.columns; ++j, u += one.pivots)
+      subtract(y, one.pivots, u, group(&x_[at(columns[j]) * C]));
     for (std::size_t p = one.pivots; p-- > 0;) {
       const Scalar* own = factors_.data() + one.values + p * one.rows;
-      y[p] /= own[p];
-      for (std::size_t i = 0; i < p; ++i) y[i] = minus_product(y[i], own[i], y[p]);
-      x_[at(columns[p])] = y[p];
+      for (std::size_t c = 0; c < C; ++c) y[p * C + c] /= own[p];
+      subtract(y, p, own, group(y + p * C));
+      std::copy_n(y + p * C, C, &x_[at(columns[p]) * C]);
     }
   }
-  for (std::size_t i = 0; i < n; ++i) b[i] = x_[at(tree_.place[i])];
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t c = 0; c < C; ++c) b[c * n + i] = x_[at(tree_.place[i]) * C + c];
 }
 
 template class SparseLu<double>;

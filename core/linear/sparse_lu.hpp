@@ -37,8 +37,8 @@ class SparseLu {
   void analyse(const Pattern& A);
   /// `values`: the entries of A, in the order of the pattern, and finite. False: A is singular.
   [[nodiscard]] bool factor(const std::vector<Scalar>& values);
-  /// A x = b, x in place of b.
-  void solve(Scalar* b);
+  /// B becomes A⁻¹ B, m columns of n numbers one behind the other.
+  void solve(Scalar* b, std::size_t m);
 
  private:
   struct Front {
@@ -46,6 +46,8 @@ class SparseLu {
     std::size_t values, labels;         // where its factors and labels are
   };
 
+  template <std::size_t C>
+  void solve_few(Scalar* b);
   void assemble(std::size_t f, const std::vector<Scalar>& values);
 
   std::size_t eliminate(std::size_t complete);
@@ -78,7 +80,7 @@ class SparseLu {
   std::vector<Scalar> left_values_;
   std::vector<int> left_labels_;
   std::vector<int> saved_rows_;
-  std::vector<Scalar> x_, y_;
+  std::vector<Scalar> x_, y_;  // of columns side by side
 };
 
 }  // namespace invariode

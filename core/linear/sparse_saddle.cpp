@@ -115,7 +115,7 @@ void SparseSaddle::substitute(const Sparse& A, const Vector& p, const Vector& q)
   if (!diagonal_) {
     both_.assign(p.begin(), p.end());
     both_.insert(both_.end(), q.begin(), q.end());
-    whole_.solve(both_.data());
+    whole_.solve(both_.data(), 1);
     a_ = Eigen::Map<const Vector>(both_.data(), n);
     lambda_ = Eigen::Map<const Vector>(both_.data() + n, k);
     return;

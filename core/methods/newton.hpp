@@ -151,10 +151,10 @@ class AgingJacobian {
   /// b becomes the solution with the factors, of each block of a part for itself.
   template <class Scalar>
   void solve_blocks(Factors<Scalar>& factors, Scalar* b, const Part& part) {
-    for (const std::size_t block : system_.coupled(part)) {
-      count_solve();
-      factors.solve(b + block);
-    }
+    const Part blocks = system_.coupled(part);
+    if (blocks.empty()) return;
+    work_.solves += static_cast<std::int64_t>(blocks.count());
+    factors.solve(b + blocks.first, blocks.count());
   }
   /// Solves with the matrix of the whole system, linearized at (t, Y), where its value is `f`: M − c J, and below it
   /// the derivatives of the slopes of the sensitivities with respect to y.

@@ -67,6 +67,7 @@ struct Part {
   [[nodiscard]] Iterator begin() const { return {first, n}; }
   [[nodiscard]] Iterator end() const { return {stop, n}; }
   [[nodiscard]] std::size_t size() const { return stop - first; }
+  [[nodiscard]] std::size_t count() const { return size() / n; }
   [[nodiscard]] bool empty() const { return first >= stop; }
   [[nodiscard]] bool of_state() const { return first == 0; }
 };

@@ -124,7 +124,7 @@ void factor_dense(std::size_t n, double unit, std::mt19937& random) {
   CHECK(lu.factor());
   const Eigen::Matrix<Scalar, Eigen::Dynamic, 1> b = unit * Eigen::VectorXd::LinSpaced(index(n), 1, 2).cast<Scalar>();
   Eigen::Matrix<Scalar, Eigen::Dynamic, 1> x = b;
-  lu.solve(x.data());
+  lu.solve(x.data(), 1);
   const double bound = 10 * static_cast<double>(n) * eps * A.cwiseAbs().rowwise().sum().maxCoeff();
   CHECK((A * x - b).cwiseAbs().maxCoeff() <= bound * x.cwiseAbs().maxCoeff());
   for (const double wrong : {0.0, std::nan(""), std::numeric_limits<double>::infinity()}) {
@@ -144,7 +144,7 @@ TEST(small_dense_factors_are_backward_stable_at_every_scale) {
     }
 }
 
-/// The solution with DenseLu's factors of A, and with those of each kernel, for two right-hand sides.
+/// The solution with DenseLu's factors of A, and with those of each kernel, for right-hand sides alone and together.
 template <class Scalar>
 void compare_kernels(std::size_t n, bool singular, std::mt19937& random) {
   constexpr bool complex = !std::is_same_v<Scalar, double>;
@@ -162,7 +162,7 @@ void compare_kernels(std::size_t n, bool singular, std::mt19937& random) {
   CHECK(lu.factor() == !singular);
   const std::size_t height = (n / elimination::row_multiple + 1) * elimination::row_multiple;
   for (const elimination::Kernel* kernel : elimination::kernels()) {
-    std::vector<double> re(height * (n + 1)), im(re.size());
+    std::vector<double> re(height * (n + 7)), im(re.size());
     std::vector<std::size_t> exchanged_with(n);
     const auto set = [&](std::size_t i, std::size_t j, Scalar a) {
       re[j * height + i] = std::real(a);
@@ -172,14 +172,15 @@ void compare_kernels(std::size_t n, bool singular, std::mt19937& random) {
       for (std::size_t i = 0; i < n; ++i) set(i, j, A[j * n + i]);
     const elimination::Columns columns{.n = n, .height = height, .re = re.data(), .im = complex ? im.data() : nullptr};
     CHECK(kernel->factor(columns, exchanged_with.data()) == !singular);
-    for (int side = 0; side < (singular ? 0 : 2); ++side) {
-      std::vector<Scalar> b(n);
-      for (std::size_t i = 0; i < n; ++i) set(i, n, b[i] = Scalar(normal(random)));
-      lu.solve(b.data());
-      kernel->solve(columns, exchanged_with.data());
-      for (std::size_t i = 0; i < n; ++i) {
-        CHECK(re[n * height + i] == std::real(b[i]));
-        CHECK(im[n * height + i] == std::imag(b[i]));
+    for (const std::size_t m : {1, 2, 3, 7}) {
+      if (singular) break;
+      std::vector<Scalar> b(n * m);
+      for (std::size_t at = 0; at < n * m; ++at) set(at % n, n + at / n, b[at] = Scalar(normal(random)));
+      for (std::size_t j = 0; j < m; ++j) lu.solve(b.data() + j * n, 1);
+      kernel->solve(columns, exchanged_with.data(), m);
+      for (std::size_t at = 0; at < n * m; ++at) {
+        CHECK(re[(n + at / n) * height + at % n] == std::real(b[at]));
+        CHECK(im[(n + at / n) * height + at % n] == std::imag(b[at]));
       }
     }
   }
@@ -205,6 +206,40 @@ TEST(banded_factors_solve_in_bands_of_every_width) {
     solve_with_factors<double>(structure, 0.3, random);
     solve_with_factors<std::complex<double>>(structure, {0.3, -0.2}, random);
   }
+}
+
+/// Solutions for m columns have the bits of solutions for each of them, and a wrong column spoils no other.
+template <class Scalar>
+void solve_together(const Structure& structure, Scalar c, std::mt19937& random) {
+  std::normal_distribution<double> normal;
+  const std::unique_ptr<Factors<Scalar>> lu = make_factors<Scalar>(structure, nullptr);
+  CHECK(lu->factor(nullptr, c, random_matrix(structure, random)));
+  for (std::size_t m = 1; m <= 9; ++m) {
+    const check::Case label(structure.n, m);
+    std::vector<Scalar> together(structure.n * m);
+    for (Scalar& b : together) b = Scalar(normal(random));
+    if (m == 9) together[0] = std::numeric_limits<double>::quiet_NaN();
+    std::vector<Scalar> alone = together;
+    for (std::size_t j = 0; j < m; ++j) lu->solve(alone.data() + j * structure.n);
+    lu->solve(together.data(), m);
+    const std::size_t first = m == 9 ? structure.n : 0;
+    CHECK(std::equal(together.begin() + static_cast<std::ptrdiff_t>(first), together.end(),
+                     alone.begin() + static_cast<std::ptrdiff_t>(first)));
+    CHECK((m == 9) == !(std::abs(together[0]) >= 0));
+  }
+}
+
+TEST(right_hand_sides_together_have_the_bits_of_each_alone_in_every_structure) {
+  std::mt19937 random(6);
+  for (std::size_t n = 1; n <= 70; ++n)
+    for (const Structure& structure :
+         {Structure{Kind::dense, n}, Structure{Kind::sparse, n}, Structure{Kind::banded, n, 0, 0},
+          Structure{Kind::banded, n, std::min(n - 1, n % 7), std::min(n - 1, n % 5)},
+          Structure{Kind::banded, n, std::min<std::size_t>(n - 1, 14), std::min<std::size_t>(n - 1, 12)}}) {
+      const check::Case label(name_of(structure.kind), structure.lower);
+      solve_together<double>(structure, 0.3, random);
+      solve_together<std::complex<double>>(structure, {0.3, -0.2}, random);
+    }
 }
 
 /// v -> A v

@@ -13,6 +13,7 @@
 #include <limits>
 
 #include "linear/elimination/elimination.hpp"
+#include "linear/side_by_side.hpp"
 #include "run/lanes/pack.hpp"
 
 namespace invariode::elimination::INVARIODE_LANES {
@@ -122,13 +123,14 @@ void subtract_product(const Columns& a, Range rows, Range columns, Range k) {
   }
 }
 
-/// A(rows, column) −= A(rows, k) A(k, column), in tall tiles: a column is read once, and in long stretches.
-template <bool complex, Order order>
-void subtract_from_column(const Columns& a, Range rows, std::size_t column, Range k) {
-  constexpr std::size_t R = complex ? 4 : 8;
+/// C columns from `column` on, in as many registers whatever C is: A(rows, columns) −= A(rows, k) A(k, columns) in tall
+/// tiles, so that a column of A is read once, and in long stretches.
+template <std::size_t C, bool complex, Order order>
+void subtract_in_tall_tiles(const Columns& a, Range rows, std::size_t column, Range k) {
+  constexpr std::size_t R = (complex ? 4 : 8) / C;
   std::size_t i = rows.first;
-  for (; i + R * width <= rows.last; i += R * width) subtract_from_tile<R, 1, complex, order>(a, i, column, k);
-  for (; i < rows.last; i += width) subtract_from_tile<1, 1, complex, order>(a, i, column, k);
+  for (; i + R * width <= rows.last; i += R * width) subtract_from_tile<R, C, complex, order>(a, i, column, k);
+  for (; i < rows.last; i += width) subtract_from_tile<1, C, complex, order>(a, i, column, k);
 }
 
 /// Subtracts l_ik x_k from the entries i of a column below the diagonal, up to row `last`; x_k is its entry k.
@@ -309,35 +311,41 @@ bool factor_columns(const Columns& a, Range columns, std::size_t* exchanged_with
   return true;
 }
 
-/// L⁻¹ x in the place of x, column `column` of the matrix, a panel at a time.
-template <bool complex>
+/// L⁻¹ X in the place of X, C columns of the matrix from `column` on, a panel at a time.
+template <std::size_t C, bool complex>
 void solve_forward(const Columns& a, std::size_t column) {
-  double *re = a.re + column * a.height, *im = complex ? a.im + column * a.height : nullptr;
   for (std::size_t first = 0; first < a.n; first += panel) {
     const Range k = {first, first + panel < a.n ? first + panel : a.n};
-    for (std::size_t p = k.first; p < k.last; ++p) subtract_below<complex>(a, p, k.last, re, im);
-    if (k.last < a.n) subtract_from_column<complex, Order::ascending>(a, {k.last, a.height}, column, k);
+    for (std::size_t p = k.first; p < k.last; ++p)
+      for (std::size_t j = column; j < column + C; ++j)
+        subtract_below<complex>(a, p, k.last, a.re + j * a.height, complex ? a.im + j * a.height : nullptr);
+    if (k.last < a.n) subtract_in_tall_tiles<C, complex, Order::ascending>(a, {k.last, a.height}, column, k);
   }
 }
 
-/// U⁻¹ x in the place of x.
+/// Row p of X divided by the pivot, and subtracted from the rows above in its panel.
 template <bool complex>
-void solve_backward(const Columns& a, std::size_t column) {
+void substitute(const Columns& a, std::size_t first, std::size_t p, std::size_t column) {
   double *re = a.re + column * a.height, *im = complex ? a.im + column * a.height : nullptr;
+  const double u = a.re[p * a.height + p];
+  if constexpr (complex) {
+    const double v = a.im[p * a.height + p], x = re[p], y = im[p];
+    re[p] = x * u - y * v, im[p] = x * v + y * u;
+  } else {
+    re[p] /= u;
+  }
+  subtract_above<complex>(a, {first, p}, re, im);
+}
+
+/// U⁻¹ X in the place of X.
+template <std::size_t C, bool complex>
+void solve_backward(const Columns& a, std::size_t column) {
   for (std::size_t first = (a.n - 1) / panel * panel + panel; first > 0;) {
     first -= panel;
     const Range k = {first, first + panel < a.n ? first + panel : a.n};
-    for (std::size_t p = k.last; p-- > first;) {
-      const double u = a.re[p * a.height + p];
-      if constexpr (complex) {
-        const double v = a.im[p * a.height + p], x = re[p], y = im[p];
-        re[p] = x * u - y * v, im[p] = x * v + y * u;
-      } else {
-        re[p] /= u;
-      }
-      subtract_above<complex>(a, {first, p}, re, im);
-    }
-    subtract_from_column<complex, Order::descending>(a, {0, first}, column, k);
+    for (std::size_t p = k.last; p-- > first;)
+      for (std::size_t j = column; j < column + C; ++j) substitute<complex>(a, first, p, j);
+    subtract_in_tall_tiles<C, complex, Order::descending>(a, {0, first}, column, k);
   }
 }
 
@@ -347,22 +355,24 @@ bool factor_all(const Columns& a, std::size_t* exchanged_with) {
 }
 
 template <bool complex>
-void solve_all(const Columns& a, const std::size_t* exchanged_with) {
+void solve_all(const Columns& a, const std::size_t* exchanged_with, std::size_t m) {
   if (a.n == 0) return;
-  exchange_rows<complex>(a, exchanged_with, {0, a.n}, {a.n, a.n + 1});
-  solve_forward<complex>(a, a.n);
-  solve_backward<complex>(a, a.n);
+  exchange_rows<complex>(a, exchanged_with, {0, a.n}, {a.n, a.n + m});
+  side_by_side(m, [&a]<std::size_t C>(std::size_t j, Count<C>) {
+    solve_forward<C, complex>(a, a.n + j);
+    solve_backward<C, complex>(a, a.n + j);
+  });
 }
 
 inline bool factor(const Columns& a, std::size_t* exchanged_with) {
   return a.im == nullptr ? factor_all<false>(a, exchanged_with) : factor_all<true>(a, exchanged_with);
 }
 
-inline void solve(const Columns& a, const std::size_t* exchanged_with) {
+inline void solve(const Columns& a, const std::size_t* exchanged_with, std::size_t m) {
   if (a.im == nullptr)
-    solve_all<false>(a, exchanged_with);
+    solve_all<false>(a, exchanged_with, m);
   else
-    solve_all<true>(a, exchanged_with);
+    solve_all<true>(a, exchanged_with, m);
 }
 
 }  // namespace invariode::elimination::INVARIODE_LANES
