@@ -170,7 +170,7 @@ def _augmented(plan: Plan, y0: Array, parameters: Array) -> tuple[Array, Array |
     if plan.varied is None:
         return y0, None
     start, size = plan.varied.start.ravel(), len(y0)
-    tolerances = plan.varied.sizes.in_rows(y0, parameters).reshape(size, -1)
+    tolerances = plan.varied.sizes.at(y0, parameters).reshape(size, -1)
     return np.hstack([y0, np.broadcast_to(start, (size, len(start)))]), tolerances
 
 

@@ -76,6 +76,8 @@ class Prepared:
         The plan, which all runs have in common; `plan_of` returns that of a run.
     members : tuple of str
         The methods that take turns.
+    native : bool
+        Whether runs call no Python function.
     any_y0, any_args, any_span : bool
         Whether the plan holds for another initial state, other arguments, another interval.
     simple : bool
@@ -92,7 +94,8 @@ class Prepared:
         self._idle = deque([core])
         self._course: Course | None = None  # of the latest run without output times
         self._starts = bool(plan.bound.specs) and not all(map(_is_native, plan.bound.specs))
-        self.any_y0 = _of_any_y0(problem, plan, core.native)
+        self.native: bool = core.native
+        self.any_y0 = _of_any_y0(problem, plan, self.native)
         self.any_args = self.any_y0 and _of_any_args(problem, plan)
         self.any_span = self.any_y0 and _of_any_span(problem, plan)
         self._parameters, self._complex = plan.functions.parameters.size > 0, plan.functions.complex

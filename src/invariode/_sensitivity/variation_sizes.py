@@ -21,17 +21,18 @@ class Sizes(NamedTuple):
     weights: Weights  # weights of y in the error test
     #: Absolute tolerances of y, (n,); None with pure relative control of a component, whose tolerance follows from y0
     absolute: Array | None
-    #: Positions of the parameters' values among the numbers of the arguments, or among the initial values
-    places: list[int]
+    #: Positions of the parameters' values among the numbers of the arguments and the initial values behind them
+    places: Array
 
     @classmethod
     def of(
         cls, wanted: Sensitivities, names: Sequence[ParameterName], weights: Weights, args: tuple[object, ...], n: int
     ) -> Sizes:
         """Return the sizes for a problem with these arguments."""
-        places = [place_of(args, one.index, one.item) if one.kind == "args" else one.index for one in names]
+        m = place_of(args, len(args), None)
+        places = [place_of(args, one.index, one.item) if one.kind == "args" else m + one.index for one in names]
         absolute = np.full(n, weights.rtol * weights.threshold)
-        return cls(wanted, names, weights, absolute if absolute.all() else None, places)
+        return cls(wanted, names, weights, absolute if absolute.all() else None, np.array(places))
 
     @property
     def of_any_start(self) -> bool:
@@ -48,11 +49,11 @@ class Sizes(NamedTuple):
         """The sizes of the parameters, of the shape (..., k) of their values."""
         return self.wanted.sizes(self.names, self._default(np.abs(values), n))
 
-    def in_rows(self, y0: Array, numbers: Array) -> Array:
-        """Return the tolerances of ∂y/∂p, of shape (N, k, n), for rows of initial values and of the numbers of the
-        arguments."""
-        pairs = zip(self.names, self.places, strict=True)
-        return self.tolerances(y0, np.stack([(numbers if one.kind == "args" else y0)[:, i] for one, i in pairs], 1))
+    def at(self, y0: Array, numbers: Array) -> Array:
+        """Return the tolerances of ∂y/∂p, of shape (..., k, n), for initial values (..., n) and the numbers (..., m) of
+        the arguments."""
+        of_args = all(one.kind == "args" for one in self.names)
+        return self.tolerances(y0, (numbers if of_args else np.concatenate([numbers, y0], axis=-1))[..., self.places])
 
     def _default(self, sizes: Array, n: int) -> Array:
         """|p|, 1 of a parameter that is zero; of initial values at least atol / rtol."""
@@ -60,7 +61,8 @@ class Sizes(NamedTuple):
             if one.kind != "args":
                 floor = np.broadcast_to(self.weights.threshold, (n,))
                 sizes[..., j] = np.maximum(sizes[..., j], floor[one.index])
-        sizes[sizes == 0] = 1
+        if np.count_nonzero(sizes) < sizes.size:
+            sizes[sizes == 0] = 1
         return sizes
 
     def _of_state(self, y0: Array) -> Array:

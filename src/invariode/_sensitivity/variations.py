@@ -98,8 +98,7 @@ class Variations:
         if self._same_tolerances is not None:
             return self._same_tolerances
         numbers = np.array(args) if all(type(one) is float for one in args) else layout_of(args).numbers
-        pairs = zip(self.sizes.names, self.sizes.places, strict=True)
-        return self.sizes.tolerances(y, np.array([(numbers if one.kind == "args" else y)[i] for one, i in pairs]))
+        return self.sizes.at(y, numbers)
 
     def augmented(self, y: Array, args: tuple[Any, ...] | None = None, dy0dp: Any = None) -> Array:
         """Return Y = (y, S) at the start y, with ∂y0/∂p for these arguments, or the given one; default: the plan's."""

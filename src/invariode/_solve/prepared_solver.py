@@ -35,6 +35,8 @@ class PreparedSolver:
         The problem.
     method : str
         The method as given.
+    native : bool
+        True if runs call no Python function.
     """
 
     def __init__(self, problem: Problem, method: MethodName, options: Options) -> None:
@@ -42,6 +44,7 @@ class PreparedSolver:
         self.method = method
         self._options = keeping_arrays(options)
         prepared = _prepared(problem, method, self._options)
+        self.native = prepared.native
         #: The problem's own interval and output times, which those of its kind do not share.
         course = prepared.course(problem.t_span, problem.y0, self._options.get("t_eval"))
         self._shared = OnCourse(prepared, problem, course)

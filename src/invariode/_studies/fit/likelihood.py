@@ -147,6 +147,7 @@ class FittedModel:
         self.unit = float(np.sqrt(np.mean(self._compared**2))) or 1.0 if unknown else 1.0
         known = [np.full(len(one.values), self.unit) if one.sigma is None else one.sigma for one in series]
         self._factors = np.concatenate(known)
+        self._logs_of_sigma = np.log(self._factors).sum()
         self.size = len(self.measured)
         self.failures: Counter[str] = Counter()
         self.runs = 0
@@ -202,7 +203,7 @@ class FittedModel:
                 sigma[data] *= value
                 spread[data] += slope / value
                 levels.append(NoiseLevel(data, value, slope))
-        model, rows = np.concatenate(values), np.concatenate(slopes)
+        model, rows = _joined(values), _joined(slopes)
         compared = self._scaled(model)
         if isinstance(compared, Failed):
             return compared
@@ -234,14 +235,15 @@ class FittedModel:
 
         The density is exp(-r²/2) / (√(2π) σ), or exp(-|r|) / (2 σ), of logarithms divided by the datum.
         """
-        r = np.abs(at.difference / sigma)
-        exponents = float((np.where(self.laplace, r, 0.5 * r**2) if self.has_laplace else 0.5 * r**2).sum())
-        return -exponents - float(np.log(sigma).sum() + self._logs_of_data) - self._log_factors
+        r = at.residuals if sigma is at.sigma else at.difference / sigma
+        exponents = float((np.where(self.laplace, np.abs(r), 0.5 * r**2) if self.has_laplace else 0.5 * r**2).sum())
+        logs = self._logs_of_sigma if sigma is self._factors else np.log(sigma).sum()
+        return -exponents - float(logs + self._logs_of_data) - self._log_factors
 
     def gradient(self, at: ModelValues, variance: float = 1.0) -> Array:
         """Return the gradient of the log-likelihood for the free parameters, (k,)."""
         r = at.residuals
-        found: Array = -at.jacobian.T @ (np.where(self.laplace, np.sign(r), r) if self.has_laplace else r) / variance
+        found: Array = at.jacobian.T @ (np.where(self.laplace, np.sign(r), r) if self.has_laplace else r) / -variance
         if at.spread is not None:
             found += at.spread.T @ (np.where(self.laplace, np.abs(r), r**2) / variance - 1.0)
         return found
@@ -260,6 +262,10 @@ class FittedModel:
             return 1.0
         degrees = self.size - unknowns
         return float((at.residuals**2).sum()) / degrees if degrees > 0 else math.nan
+
+
+def _joined(parts: list[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _is_relative(series: Sequence[Any], absolute_sigma: bool) -> bool:

@@ -46,8 +46,8 @@ class Objective:
         self.bounds = [one.parameter.limits for one in model.space.free]
         limits = np.reshape(self.bounds, (-1, 2))
         positive = np.nextafter(0.0, 1.0)  # the least value of parameters that have logarithms
-        self._lower = np.where([one.log for one in model.space.free], np.maximum(limits[:, 0], positive), limits[:, 0])
-        self._upper = limits[:, 1]
+        lower = np.where([one.log for one in model.space.free], np.maximum(limits[:, 0], positive), limits[:, 0])
+        self._limits = [*zip(lower.tolist(), limits[:, 1].tolist(), strict=True)]
 
     @property
     def failures(self) -> dict[str, int]:
@@ -66,15 +66,18 @@ class Objective:
         if free.shape != (len(self.names),):
             raise ValueError(f"x must hold the {len(self.names)} parameters {', '.join(self.names)}, got {free.shape}")
         model = self._model
-        inside = ((self._lower <= free) & (free <= self._upper)).all()
+        inside = all(low <= value <= high for value, (low, high) in zip(free.tolist(), self._limits, strict=True))
         at = model.evaluate(free) if inside else None
         if not isinstance(at, ModelValues):
             return -np.inf, np.full(len(free), np.nan)
-        variance, priors = model.variance(at), model.space.priors(at.free)
-        value = model.log_likelihood(at, at.sigma * math.sqrt(variance)) + priors.log_factor - priors.cost
-        gradient = model.gradient(at, variance)
-        gradient += priors.slope_of_factor - priors.slopes.T @ priors.residuals
-        return value - 0.5 * len(priors.residuals) * math.log(2 * math.pi), gradient
+        variance = model.variance(at)
+        sigma = at.sigma * math.sqrt(variance) if model.relative else at.sigma
+        value, gradient = model.log_likelihood(at, sigma), model.gradient(at, variance)
+        if model.space.has_priors:
+            priors = model.space.priors(at.free)
+            value = value + priors.log_factor - priors.cost - 0.5 * len(priors.residuals) * math.log(2 * math.pi)
+            gradient += priors.slope_of_factor - priors.slopes.T @ priors.residuals
+        return value, gradient
 
     def __repr__(self) -> str:
         return f"Objective({', '.join(self.names)}; {self._model.size} data)"

@@ -270,6 +270,12 @@ class Space:
         ]
         if not self.free:
             raise ValueError("all parameters are fixed by equals: there is nothing to fit")
+        #: By experiment: places of its parameters among the free ones, with their slopes, if each is one of these.
+        self._places: list[tuple[Array, Array] | None] = []
+        for rows in self._rows:
+            places_of = np.array([row for row in rows if isinstance(row, int)], dtype=int)
+            complete = len(places_of) == len(rows)
+            self._places.append((places_of, np.eye(len(self.free))[places_of]) if complete else None)
 
     def _row(self, name: str, e: int, places: Mapping[tuple[str, int | None], int]) -> int | _Fixed | _Tied:
         one = self._parameters[name]
@@ -297,6 +303,8 @@ class Space:
 
     def local(self, e: int, free: Array) -> Local:
         """Return the parameters of an experiment at these values of the free ones."""
+        if (found := self._places[e]) is not None:
+            return Local(free[found[0]], found[1])
         rows = self._rows[e]
         values, slopes = np.zeros(len(rows)), np.zeros((len(rows), len(free)))
         for i, row in enumerate(rows):
@@ -362,6 +370,10 @@ class Space:
     def _no_priors(self) -> Priors:
         k = len(self.free)
         return Priors(np.zeros(0), np.zeros((0, k)), 0.0, np.zeros(k))
+
+    @property
+    def has_priors(self) -> bool:
+        return bool(self._priors)
 
     def priors(self, free: Array) -> Priors:
         """Return the priors at these values."""

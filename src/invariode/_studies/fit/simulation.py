@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,14 +77,23 @@ class _Runs:
         return self._run(given, start, dy0dp)
 
     def _run(self, problem: Problem, start: _RunStart, dy0dp: Array | None) -> Solution | Failed:
+        solver = self._solvers.get(problem)
         try:
-            with quietly(), warnings.catch_warnings(), np.errstate(all="ignore"):
-                warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, in functions far from their domain
-                solver = self._solvers.find(problem, lambda: problem.prepare(self._method, **self._options))
+            with quietly(), nullcontext() if solver is not None and solver.native else _without_warnings_of_numpy():
+                if solver is None:
+                    solver = self._solvers[problem] = problem.prepare(self._method, **self._options)
                 sol = solver(args=start.args, y0=start.y0, dy0dp=dy0dp)
         except InvariantError as error:
             return Failed(str(error))
-        return sol if sol.success else Failed(sol.message)
+        return sol if sol["success"] else Failed(sol.message)
+
+
+@contextmanager
+def _without_warnings_of_numpy() -> Iterator[None]:
+    """Suppress the warnings of functions far from their domain."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
 
 
 class Simulation:
@@ -134,6 +143,11 @@ class Simulation:
         self._rows = np.array([one.row for one in observed for _ in one.places], dtype=int)
         self._places = np.array([place for one in observed for place in one.places], dtype=int)
         self._events = [one for one in experiment.series if one.row >= of_events]
+        #: Of data that are components of y at finite times: their components and outputs.
+        self._direct: tuple[Array, Array] | None = None
+        if self._watch is None and len(finite) == len(experiment.data.t):
+            components = np.array(experiment.observation.components, dtype=int)
+            self._direct = components[self._rows], self._which[self._places]
         #: Columns of the derivatives of runs: numbers in args, each with its parameter, or initial values.
         self._columns = self._moving()
         #: Parameters in args on which the initial value may depend, and whether the columns are all parameters.
@@ -221,9 +235,9 @@ class Simulation:
 
     @staticmethod
     def _values(settings: ParameterPlaces, problem: Problem, values: Array) -> tuple[tuple[Any, ...], Array]:
-        return with_values(
-            problem.args, problem.y0, [one for _, one in settings.entries], values[[j for j, _ in settings.entries]]
-        )
+        numbers = values.tolist()
+        entries = settings.entries
+        return with_values(problem.args, problem.y0, [one for _, one in entries], [numbers[j] for j, _ in entries])
 
     def _start(self, values: Array, slopes: bool) -> _RunStart | Failed:
         """Return the start of a run, after the pre-equilibration if there is one."""
@@ -325,13 +339,19 @@ class Simulation:
             sol = self._runs(self._times, start)
             if isinstance(sol, Failed):
                 return sol
-            if len(sol.t) < len(self._times):
+            if len(sol["t"]) < len(self._times):
                 return Failed(f"the run ended at t = {sol.t_end:.6g}, before the last datum")
-        curves = self._all_curves(sol, start, values) if len(experiment.data.t) else None
-        if isinstance(curves, Failed):
-            return curves
         k = len(values) if slopes else 0
-        every = np.zeros((0, 1 + k)) if curves is None else curves.at(self._rows, self._places)
+        curves: _ObservedCurves | Failed | None = None
+        if sol is not None and self._direct is not None:
+            every = self._components(sol, start, k)
+        elif len(experiment.data.t) == 0:
+            every = np.zeros((0, 1 + k))
+        else:
+            curves = self._all_curves(sol, start, values)
+            if isinstance(curves, Failed):
+                return curves
+            every = curves.at(self._rows, self._places)
         for one in self._events:
             occurrences = self._occurrences(sol, start, one, k)
             if isinstance(occurrences, Failed):
@@ -342,11 +362,21 @@ class Simulation:
         if experiment.sigma_function is None:
             return Simulated(every[:, 0], every[:, 1:])
         sigma = np.eye(1, 1 + k).repeat(len(every), axis=0)
-        if curves is not None:
+        if isinstance(curves, _ObservedCurves):
             sigma[: len(self._rows)] = curves.at(len(experiment.data.values) + self._rows, self._places)
         if not (np.isfinite(sigma).all() and (sigma[:, 0] > 0).all()):
             return Failed("sigma is not positive and finite")
         return Simulated(every[:, 0], every[:, 1:], sigma[:, 0], sigma[:, 1:])
+
+    def _components(self, sol: Any, start: _RunStart, k: int) -> Array:
+        """Return the components of y that were measured, where they were, with their derivatives, (N, 1 + k)."""
+        assert self._direct is not None
+        component, output = self._direct
+        every = np.zeros((len(component), 1 + k))
+        every[:, 0] = sol["y"][component, output]
+        if k and self._columns:
+            every[:, 1:] = self._parameters(sol.sensitivities[component, :, output], start, k)
+        return every
 
     def _all_curves(self, sol: Any, start: _RunStart, values: Array) -> _ObservedCurves | Failed:
         """Return the observed quantities at the times of the data; at infinity in the steady state."""
@@ -369,8 +399,7 @@ class Simulation:
         return self._curves(t, y[:, which], None if tangent is None else tangent[:, which], values, start)
 
     def _tangent(self, sol: Any, start: _RunStart, k: int) -> Array:
-        none = np.zeros((*sol.y.shape, 0))
-        S = sol.sensitivities.swapaxes(1, 2) if self._columns else none
+        S = sol.sensitivities.swapaxes(1, 2) if self._columns else np.zeros((*sol.y.shape, 0))
         return self._parameters(S, start, k)
 
     def _curves(self, t: Array, y: Array, tangent: Array | None, values: Array, start: _RunStart) -> _ObservedCurves:
