@@ -461,7 +461,7 @@ class _Adjoint:
         sizes = Sizes.of(wanted, self._names, of_y, problem.args, len(problem.y0))
         values = values_of(problem.args, problem.y0, self._names)
         forward = sizes.tolerances(problem.y0, values) @ shares.sum(axis=0)
-        least = _LEAST_OF_G * of_y.rtol * size / sizes.of_parameters(values, self.n)
+        least = _LEAST_OF_G * of_y.rtol * size / sizes.of_parameters(values)
         self._of_quadratures = np.maximum(np.maximum(forward, least) / of_y.rtol, np.finfo(float).tiny)
 
     def rates(self, piece: _Piece, s: float, mu: Array) -> Array:

@@ -21,18 +21,22 @@ class Sizes(NamedTuple):
     weights: Weights  # weights of y in the error test
     #: Absolute tolerances of y, (n,); None with pure relative control of a component, whose tolerance follows from y0
     absolute: Array | None
-    #: Positions of the parameters' values among the numbers of the arguments and the initial values behind them
+    #: Positions of the parameters' values: among the numbers of the arguments, or from the end of the initial values
     places: Array
+    floors: Array  # the least sizes of the parameters: atol / rtol of initial values, (k,)
+    of_args: bool  # no parameter is an initial value
 
     @classmethod
     def of(
         cls, wanted: Sensitivities, names: Sequence[ParameterName], weights: Weights, args: tuple[object, ...], n: int
     ) -> Sizes:
         """Return the sizes for a problem with these arguments."""
-        m = place_of(args, len(args), None)
-        places = [place_of(args, one.index, one.item) if one.kind == "args" else m + one.index for one in names]
+        places = [place_of(args, one.index, one.item) if one.kind == "args" else one.index - n for one in names]
         absolute = np.full(n, weights.rtol * weights.threshold)
-        return cls(wanted, names, weights, absolute if absolute.all() else None, np.array(places))
+        threshold = np.broadcast_to(weights.threshold, (n,))
+        floors = np.array([0.0 if one.kind == "args" else threshold[one.index] for one in names])
+        of_args = all(one.kind == "args" for one in names)
+        return cls(wanted, names, weights, absolute if absolute.all() else None, np.array(places), floors, of_args)
 
     @property
     def of_any_start(self) -> bool:
@@ -42,28 +46,22 @@ class Sizes(NamedTuple):
 
     def tolerances(self, y0: Array, values: Array) -> Array:
         """Return the tolerances of ∂y/∂p, of shape (..., k, n), for values (..., k) of the parameters."""
-        scale = self.of_parameters(values, y0.shape[-1])
-        return np.ascontiguousarray(self._of_state(y0)[..., None, :] / scale[..., None])
+        scale = self.of_parameters(values)
+        return np.divide(self._of_state(y0)[..., None, :], scale[..., None], order="C")
 
-    def of_parameters(self, values: Array, n: int) -> Array:
-        """The sizes of the parameters, of the shape (..., k) of their values."""
-        return self.wanted.sizes(self.names, self._default(np.abs(values), n))
+    def of_parameters(self, values: Array) -> Array:
+        """The sizes of the parameters, of the shape (..., k) of their values; default: |p|, 1 of one that is zero, and
+        of initial values at least atol / rtol."""
+        sizes = np.abs(values) if self.of_args else np.maximum(np.abs(values), self.floors)
+        if np.count_nonzero(sizes) < sizes.size:
+            sizes[sizes == 0] = 1
+        return self.wanted.sizes(self.names, sizes)
 
     def at(self, y0: Array, numbers: Array) -> Array:
         """Return the tolerances of ∂y/∂p, of shape (..., k, n), for initial values (..., n) and the numbers (..., m) of
         the arguments."""
-        of_args = all(one.kind == "args" for one in self.names)
-        return self.tolerances(y0, (numbers if of_args else np.concatenate([numbers, y0], axis=-1))[..., self.places])
-
-    def _default(self, sizes: Array, n: int) -> Array:
-        """|p|, 1 of a parameter that is zero; of initial values at least atol / rtol."""
-        for j, one in enumerate(self.names):
-            if one.kind != "args":
-                floor = np.broadcast_to(self.weights.threshold, (n,))
-                sizes[..., j] = np.maximum(sizes[..., j], floor[one.index])
-        if np.count_nonzero(sizes) < sizes.size:
-            sizes[sizes == 0] = 1
-        return sizes
+        every = numbers if self.of_args else np.concatenate([numbers, y0], axis=-1)
+        return self.tolerances(y0, every.take(self.places, axis=-1))
 
     def _of_state(self, y0: Array) -> Array:
         """The absolute tolerances of y. Pure relative control, atol = 0, is not possible for S, which may begin at 0:
