@@ -211,9 +211,9 @@ def of_some_hundred_steps(method):
     return {"rtol": rtol, "atol": rtol / 100}
 
 
-@pytest.mark.parametrize("method", METHODS)
+@families
 def test_checkpoints_change_no_bit_of_the_gradient(method):
-    """A long run, where invariants are held, with costs at several times and an integral."""
+    """A long run of each kind of memory, where invariants are held, with costs at several times and an integral."""
     given = {"t_span": (0, 8), "invariants": conserved} | of_some_hundred_steps(method)
     whole = solved(method, **given)
     sol = solved(method, **given, keep="end", **CHECKPOINTS)
