@@ -88,7 +88,7 @@ CLOSE = 2e-5
 
 @pytest.mark.filterwarnings("ignore::invariode.AccuracyWarning")  # of differences, where f is not traced
 @dealt(
-    2 * len(METHODS) * len(SINGULAR) // 3,
+    len(METHODS) * len(SINGULAR) // 2,
     method=METHODS,
     name=SINGULAR,
     form=["Python", "compiled", "untraced"],
