@@ -1,19 +1,20 @@
 #include "decompositions.hpp"
 
-#include <Eigen/LU>
 #include <Eigen/QR>
-#include <Eigen/SVD>
 
 namespace invariode::test {
+namespace {
 
-Eigen::MatrixXd pseudoinverse(const Eigen::MatrixXd& A) { return A.completeOrthogonalDecomposition().pseudoInverse(); }
-
-Eigen::VectorXd smallest_solution(const Eigen::MatrixXd& A, const Eigen::VectorXd& b) {
-  return A.completeOrthogonalDecomposition().solve(b);
+Eigen::MatrixXd solved(const Eigen::MatrixXd& A, const Eigen::MatrixXd& B) {
+  return A.completeOrthogonalDecomposition().solve(B);
 }
 
-Eigen::MatrixXd null_space(const Eigen::MatrixXd& A) { return A.fullPivLu().kernel(); }
+}  // namespace
 
-Eigen::VectorXd singular_values(const Eigen::MatrixXd& A) { return A.jacobiSvd().singularValues(); }
+Eigen::MatrixXd pseudoinverse(const Eigen::MatrixXd& A) {
+  return solved(A, Eigen::MatrixXd::Identity(A.rows(), A.rows()));
+}
+
+Eigen::VectorXd smallest_solution(const Eigen::MatrixXd& A, const Eigen::VectorXd& b) { return solved(A, b); }
 
 }  // namespace invariode::test

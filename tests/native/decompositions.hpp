@@ -1,5 +1,5 @@
 #pragma once
-// Eigen's decompositions for the references of several tests. They take long to compile, so they are compiled once.
+// Eigen's decomposition for the references of several tests. It takes long to compile, so that is done once.
 
 #include <Eigen/Core>
 
@@ -9,9 +9,5 @@ namespace invariode::test {
 Eigen::MatrixXd pseudoinverse(const Eigen::MatrixXd& A);
 /// A⁺ b: the least squares solution of A x = b that has the smallest norm.
 Eigen::VectorXd smallest_solution(const Eigen::MatrixXd& A, const Eigen::VectorXd& b);
-/// A basis of the null space of A, in columns.
-Eigen::MatrixXd null_space(const Eigen::MatrixXd& A);
-/// In descending order.
-Eigen::VectorXd singular_values(const Eigen::MatrixXd& A);
 
 }  // namespace invariode::test

@@ -82,9 +82,9 @@ struct Sample {
     Vector w(y.size());
     weights.fill(from.data(), y.data(), w.data());
     const RowMajor rows = (J * w.asDiagonal()).rowwise().normalized();
-    const Vector singular = singular_values(rows);
+    const double condition = rows.norm() * pseudoinverse(rows).norm();
     const double size = 1 + y.cwiseQuotient(w).cwiseAbs().maxCoeff() + difference(y, project());
-    return 20 * eps * std::pow(singular[0] / singular[singular.size() - 1], power) * size;
+    return 20 * eps * std::pow(condition, power) * size;
   }
 
   std::mt19937 random;

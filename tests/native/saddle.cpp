@@ -97,7 +97,7 @@ TEST(a_mass_need_be_definite_only_where_the_constraints_allow_motion) {
 TEST(a_motion_without_mass_is_not_determined) {
   for_samples([](const Sample& s) {
     Sample massless = s;
-    const Matrix free = test::null_space(s.A).col(0).normalized();
+    const Matrix free = (Matrix::Identity(6, 6) - test::pseudoinverse(s.A) * s.A).col(0).normalized();
     const Matrix P = Matrix::Identity(6, 6) - free * free.transpose();
     massless.M = P * s.M * P;
     const ConstrainedSolution found = massless.solve();
