@@ -359,9 +359,10 @@ class Stepper {
   }
   int visit(visitproc visit, void* arg) const { return visit_all(visit, arg, owner_); }
 
-  /// Starts again at another point, to another end, with another size of the first step; 0: the method's own choice.
-  /// What the former run has found is gone.
-  void restart(double t0, double tf, nb::handle y0, double first_step) {
+  /// Starts again at another point, to another end, with a size of the first step that a former run has found; 0: the
+  /// method's own choice.
+  /// What the former run has found is gone. Returns the state of the run.
+  nb::str restart(double t0, double tf, nb::handle y0, double first_step) {
     if (busy_) throw being_advanced();
     Settings settings = solver_.settings();
     settings.t0 = t0;
@@ -370,6 +371,8 @@ class Stepper {
     nb::cast<BoundSolver&>(owner_).course.reset();
     solver_.cover(std::move(settings));
     begin(y0);
+    if (first_step > 0) integration().trust_first_step();
+    return state();
   }
 
   /// Goes on by one accepted step; what the state is then, tells why not.
@@ -385,15 +388,15 @@ class Stepper {
     });
   }
   /// Goes on until t is reached or passed, or the run has ended, by `most` accepted steps at most. Returns their
-  /// number.
-  std::int64_t advance(double t, std::int64_t most) {
+  /// number, and `remarkable`.
+  nb::tuple advance(double t, std::int64_t most) {
     const std::int64_t before = integration().counts().steps;
     const auto made = [&] { return integration().counts().steps - before; };
     while (integration().state() == State::running && is_ahead(t) && made() < most) {
       step();
       if (PyErr_CheckSignals() != 0) throw nb::python_error();
     }
-    return made();
+    return nb::make_tuple(made(), remarkable());
   }
 
   /// The continuous solution over the last step.
@@ -415,6 +418,7 @@ class Stepper {
     return state_array(last_->at({&t, 1}, problem).data(), size(), solver_.problem().complex);
   }
 
+  [[nodiscard]] nb::str state() { return name_object(integration().state()); }
   [[nodiscard]] nb::object y() { return state_array(integration().y(), size(), solver_.problem().complex); }
   [[nodiscard]] double t_old() const { return t_old_; }
   [[nodiscard]] Integration& integration() { return run_->integration(); }
@@ -555,12 +559,13 @@ void define_steps_of_stepper(nb::class_<Stepper>& stepper) {
           nb::arg("solver"), nb::arg("y0"), "Starts at (t0, y0).")
       .def("restart", &Stepper::restart, nb::lock_self(), nb::arg("t0"), nb::arg("tf"), nb::arg("y0"),
            nb::arg("first_step"),
-           "Starts again at (t0, y0), with the end tf; first_step: 0 if the method is to choose it. The run must not "
-           "have times of output.")
+           "Starts again at (t0, y0), with the end tf, and returns the state; first_step: what a former run has found, "
+           "or 0 if the method is to choose it. The run must not have times of output.")
       .def("step", &Stepper::step, nb::lock_self(), "Goes on by one accepted step, if it can: see `state`.")
       .def("advance", &Stepper::advance, nb::lock_self(), nb::arg("t"), nb::arg("most"),
+           nb::sig("def advance(self, t: float, most: int) -> tuple[int, bool]"),
            "Goes on by accepted steps, at most so many, until t is reached or passed or the run has ended. Returns how "
-           "many steps it has made.")
+           "many steps it has made, and `remarkable`.")
       .def("interpolant", &Stepper::interpolant, nb::lock_self(), "The continuous solution over the last step.")
       .def(
           "at", &Stepper::at, nb::lock_self(), nb::arg("t"), nb::arg("problem").none(),
@@ -569,8 +574,10 @@ void define_steps_of_stepper(nb::class_<Stepper>& stepper) {
           "not within it.")
       .def("result", &Stepper::result, nb::lock_self(),
            "Return the result of the run so far, and why it ended, if it has.")
+      .def_prop_ro("state", &Stepper::state, nb::lock_self())
       .def_prop_ro(
-          "state", [](Stepper& s) { return name_object(s.integration().state()); }, nb::lock_self())
+          "point", [](Stepper& s) { return nb::make_tuple(s.integration().t(), s.y(), s.state()); }, nb::lock_self(),
+          nb::sig("def point(self) -> tuple[float, numpy.ndarray, str]"), "t, y and the state, at one time.")
       .def_prop_ro(
           "t", [](Stepper& s) { return s.integration().t(); }, nb::lock_self())
       .def_prop_ro("t_old", &Stepper::t_old, nb::lock_self(), "Time at which the last accepted step began.")

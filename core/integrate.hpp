@@ -76,6 +76,8 @@ class Integration {
   void poll();
 
   State start(const double* y0);
+  /// After `start`: see `Step::trust_first_step`.
+  void trust_first_step() { step_->trust_first_step(); }
   /// Instead of `start`: goes on from the memory that `state` has read, as the run would have that wrote it. `anew`:
   /// the method is to start again, with `Settings::first_step` if it is given.
   State resume(bool anew);

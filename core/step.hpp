@@ -100,6 +100,9 @@ class Step : public StepReport, public Archived {
   /// There will be no further attempt: memory that only attempts need may be given back. The point reached, the slope
   /// there and `state` remain.
   virtual void end_attempts() {}
+  /// The size of the first step is what a run that ended at the start has found: this is no start at rest, beside
+  /// which methods look at f.
+  virtual void trust_first_step() {}
 
   /// The method as one that consists of several; null: it is one.
   [[nodiscard]] virtual CompositeInterface* composite() { return nullptr; }

@@ -189,6 +189,28 @@ class TestStepping:
         assert run.integrate(1.0) is y
 
 
+@pytest.mark.parametrize("method", PAIRS)
+def test_short_calls_in_a_row_cost_equally_many_evaluations(method):
+    """Each restarts, with the size that the one before has found: no start is judged as one at rest, beside which f is
+    looked at, however short the call."""
+    calls = 0
+
+    def circle(t, y):
+        nonlocal calls
+        calls += 1
+        return [y[1], -y[0]]
+
+    run = iv.ode(circle).set_integrator(method).set_initial_value([1.0, 0.0])
+    run.integrate(1e-3)
+    counts = set()
+    for _ in range(60):
+        calls = 0
+        run.integrate(run.t + 1e-3)
+        counts.add(calls)
+    assert len(counts) == 1
+    np.testing.assert_allclose(run.y, [np.cos(run.t), -np.sin(run.t)], atol=1e-6)
+
+
 class TestSolout:
     @pytest.mark.parametrize("method", PAIRS)
     def test_it_sees_the_start_and_every_step(self, method):

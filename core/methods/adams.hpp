@@ -32,6 +32,7 @@ class Adams final : public Step, public DelayInterface {
   [[nodiscard]] std::size_t max_directions() const override { return static_cast<std::size_t>(max_order_) + 1; }
   bool reject(Cause cause, double hmin) override;
   Outcome accept(const double* y1) override;
+  void trust_first_step() override { rest_.accept(); }
   void state(Archive& archive) override;
 
   [[nodiscard]] Interpolate interpolate() const override;

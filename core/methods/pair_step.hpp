@@ -36,6 +36,7 @@ class PairStep : public Step {
     return true;
   }
 
+  void trust_first_step() final { rest_.accept(); }
   void end_attempts() override { keep_only(k_[accepted_ ? last : 0]); }
 
   [[nodiscard]] Interpolate interpolate() const final { return in_turn<nested_polynomial>; }

@@ -96,7 +96,7 @@ def attempted(
 
 def _solved(task: Task, plan: Plan, means: Locally) -> Outcomes:
     means = means._replace(workers=min(means.workers, len(task.y0)))
-    core = None if type(plan.functions.fun) is FunctionType else solver(plan)  # which each row then has of its own
+    core = None if type(task.problem.fun) is FunctionType else solver(plan)  # which each row then has of its own
     if core is not None and core.native and _own_to_each(plan, task.args) is None and _fits_all(task):
         return _on_threads(task, plan, core, means)
     return _in_processes(task, plan, means)

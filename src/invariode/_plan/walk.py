@@ -34,24 +34,24 @@ class Walk:
         self.core = _core.Stepper(solver(plan), y0)
         self.forward = plan.course.forward  # the direction of integration, 1 or -1
         self._laws = plan.bound.alone(plan.y0)  # onto which the solution between steps is projected
-        self._begin()
+        self._begin(self.core.state)
 
     def restart(self, t0: float, tf: float, y0: Array, first_step: float) -> None:
-        """Start again at (t0, y0), in the same direction, with the invariants at their values so far. `first_step`: 0
-        if the method is to choose it."""
-        self.core.restart(t0, tf, y0, first_step)
-        self._begin()
+        """Start again at (t0, y0), in the same direction, with the invariants at their values so far. `first_step`:
+        the size that the run so far has found; 0 if the method is to choose it."""
+        self._begin(self.core.restart(t0, tf, y0, first_step))
 
-    def _begin(self) -> None:
+    def _begin(self, state: str) -> None:
         self._steps, self._next_look = 0, FEW_STEPS
         self._warned = self._warned_stiff = self._warned_discontinuous = False
-        if self.core.state in _REFUSALS:
+        if state in _REFUSALS:
             raise self.plan.exception(self.core.result()) or AssertionError
 
     def step(self) -> None:
         """Advance the run by one step, if it can: see `state`."""
         self.core.step()
-        self._watch(1)
+        self._steps += 1
+        self._watch(self.core.remarkable)
 
     def advance(self, t: float, most: int | None = None) -> int:
         """Advance the run by steps until t is reached or passed, or it has ended; return the number of steps, at most
@@ -61,9 +61,11 @@ class Walk:
             chunk = min(self._next_look - self._steps, _AT_ONCE)
             if most is not None:
                 chunk = min(chunk, most - taken)
-            made = self.core.advance(t, chunk)
+            made, remarkable = self.core.advance(t, chunk)
             taken += made
-            self._watch(made)
+            self._steps += made
+            if remarkable or self._steps >= self._next_look:
+                self._watch(remarkable)
             if made < chunk:
                 break
         return taken
@@ -95,16 +97,14 @@ class Walk:
         """Return the state at a time in the last step; None: it is outside, or the run has ended."""
         return self.core.at(t, self._laws)
 
-    def _watch(self, steps: int) -> None:
-        """Count steps, and warn once each if projection degrades the accuracy, if stability limits the steps, and if f
-        is discontinuous. A run may end before its bound without notice, so this is checked in steps 64, 128, 256, …
-        too."""
-        self._steps += steps
+    def _watch(self, remarkable: bool) -> None:
+        """Warn once each if projection degrades the accuracy, if stability limits the steps, and if f is discontinuous.
+        A run may end before its bound without notice, so this is checked in steps 64, 128, 256, … too."""
         if self.core.state == "running":
             if self._steps < self._next_look:
                 return
             self._next_look *= 2
-        if not self.core.remarkable:
+        if not remarkable:
             return
         run = self.core.result()
         if not self._warned:

@@ -442,9 +442,12 @@ class ode:  # noqa: N801 - SciPy's name
         stopped = solout and self._is_stopped()
         while not stopped and steps != most and state == "running":
             steps += walk.advance(target, 1 if solout else most)
-            self.t, self._y, state = core.t, core.y, core.state
+            self.t, self._y, state = core.point
             stopped = solout and state in ("running", "reached_end") and self._is_stopped()
-        self._end(walk, chosen, reached=state == "reached_end", stopped=stopped)
+        if state == "reached_end" and not stopped:  # the common case
+            self._code = chosen.codes.success
+        else:
+            self._end(walk, chosen, reached=False, stopped=stopped)
 
     def _is_stopped(self) -> bool:
         """Return whether solout ends the call at the current point."""
@@ -469,8 +472,8 @@ class ode:  # noqa: N801 - SciPy's name
         walk.advance(goal, chosen.nsteps)
         if not (step or relax) and self._has_passed(target):
             return
-        self.t, self._y = walk.t, walk.y
-        reached = walk.state == "running" and walk.forward * (goal - walk.t) <= 0
+        self.t, self._y, state = walk.core.point
+        reached = state == "running" and walk.forward * (goal - self.t) <= 0
         self._end(walk, chosen, reached=reached, stopped=False)
 
     def _end(self, walk: Walk, chosen: _Integrator, *, reached: bool, stopped: bool) -> None:
