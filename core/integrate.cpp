@@ -184,8 +184,7 @@ void Integration::nothing_to_integrate() {
 }
 
 // ------------------------------------------------------------------------------------------------------------- a step
-// The functions of every step are parts of `advance`: their calls take a twentieth of a step by Taylor series of a
-// small system (benchmarks/taylor.py).
+// The functions of every step are compiled into `advance`: in short steps of small systems calls of them would count.
 
 State Integration::run() {
   while (advance() == State::running) {

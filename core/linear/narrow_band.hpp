@@ -75,7 +75,8 @@ class NarrowBand {
   static double size(double a) { return std::abs(a); }
   static double size(const std::complex<double>& a) { return std::abs(a.real()) + std::abs(a.imag()); }
 
-  /// What a component waits for, the one before it, is at hand: not on its way through memory.
+  /// b becomes A⁻¹ b for C columns. Each component waits for the one before it, which is therefore kept at hand, and is
+  /// not on its way through memory.
   template <std::size_t C>
   void solve(Scalar* b) const {
     std::array<Scalar, C> last;

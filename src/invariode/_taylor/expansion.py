@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 #: With more conditions than this at which f changes its branch, steps do not end there.
 _MOST_CONDITIONS = 64
-#: Nanoseconds of a step besides its coefficients, of an order, and of a product in it (least squares over the bare
-#: series of several f), and the margin of the step's length in the core.
+#: Costs of a step besides its coefficients, of an order, and of a product in it, in nanoseconds of one processor: their
+#: ratios count. The margin of the step's length in the core.
 _STEP, _ORDER, _PRODUCT, _MARGIN = 90.0, 3.5, 0.1, 0.7
 #: The order is raised by two as long as this part of the cost is saved: the errors of longer steps are somewhat larger.
 _GAIN = 0.1
